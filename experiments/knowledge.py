@@ -34,7 +34,7 @@ GM_TO = "Bennu, GM to {:.0f} %"
 GM_10 = GM_TO.format(10.0)
 
 
-class Known(NamedTuple):
+class Prior(NamedTuple):
     """An entry of the scenario, its 1 sigma in the entry's unit, and where the number is from."""
 
     entry: str
@@ -47,7 +47,7 @@ class Case(NamedTuple):
 
     scenario: str
     changes: Mapping[str, Any]
-    known: Sequence[Known]
+    known: Sequence[Prior]
 
 
 GM, J2 = "body.gm_m3_s2", "body.j2"
@@ -70,70 +70,70 @@ BENNU = FLIGHT | {"risk.p_chance": 0.9}
 CASES: Mapping[str, Case] = {
     **{
         GM_TO.format(share): Case(
-            "recon_b", BENNU, [Known(GM, 0.0489 * share, f"{share:.0f} % of GM")]
+            "recon_b", BENNU, [Prior(GM, 0.0489 * share, f"{share:.0f} % of GM")]
         )
         for share in (1.0, 3.0, 10.0)
     },
     "Bennu before arrival": Case("recon_b", BENNU, [
-        Known(GM, 0.6, CHESLEY),
-        Known(J2, 0.0149, RADAR),
-        Known(RA, 8.0, NOLAN.format("pole to 4 deg") + FOUND.format("1.2 deg")),
-        Known(DEC, 4.0, NOLAN.format("pole to 4 deg") + FOUND.format("4.7 deg")),
-        Known(RATE, 0.94, NOLAN.format("period to 0.002 h") + FOUND.format("0.66 deg/day")),
-        Known(LIGHT, 0.1, ASSUMED),
+        Prior(GM, 0.6, CHESLEY),
+        Prior(J2, 0.0149, RADAR),
+        Prior(RA, 8.0, NOLAN.format("pole to 4 deg") + FOUND.format("1.2 deg")),
+        Prior(DEC, 4.0, NOLAN.format("pole to 4 deg") + FOUND.format("4.7 deg")),
+        Prior(RATE, 0.94, NOLAN.format("period to 0.002 h") + FOUND.format("0.66 deg/day")),
+        Prior(LIGHT, 0.1, ASSUMED),
     ]),
     "Bennu on approach": Case("recon_b", BENNU, [
-        Known(GM, 0.6, CHESLEY),
-        Known(J2, 0.0149, "as before arrival"),
-        Known(RA, 1.0, ASSUMED),
-        Known(DEC, 0.5, ASSUMED),
-        Known(PHASE, 1.0, ASSUMED),
-        Known(SITE, [3.0] * 3, ASSUMED),
-        Known(LIGHT, 0.1, ASSUMED),
+        Prior(GM, 0.6, CHESLEY),
+        Prior(J2, 0.0149, "as before arrival"),
+        Prior(RA, 1.0, ASSUMED),
+        Prior(DEC, 0.5, ASSUMED),
+        Prior(PHASE, 1.0, ASSUMED),
+        Prior(SITE, [3.0] * 3, ASSUMED),
+        Prior(LIGHT, 0.1, ASSUMED),
     ]),
     "Bennu after Preliminary Survey": Case("recon_b", BENNU, [
-        Known(GM, 0.006, LAURETTA.format("mass 7.329 +- 0.009 10^10 kg")),
-        Known(J2, 0.0011, "the shape of constant density has 0.0419, tracking 0.0431"),
-        Known(RA, 0.12, LAURETTA.format("pole 85.65 +- 0.12 deg")),
-        Known(DEC, 0.09, LAURETTA.format("pole -60.17 +- 0.09 deg")),
-        Known(PHASE, 0.1, ASSUMED),
-        Known(SITE, [1.0] * 3, ASSUMED),
-        Known(LIGHT, 0.05, ASSUMED),
+        Prior(GM, 0.006, LAURETTA.format("mass 7.329 +- 0.009 10^10 kg")),
+        Prior(J2, 0.0011, "the shape of constant density has 0.0419, tracking 0.0431"),
+        Prior(RA, 0.12, LAURETTA.format("pole 85.65 +- 0.12 deg")),
+        Prior(DEC, 0.09, LAURETTA.format("pole -60.17 +- 0.09 deg")),
+        Prior(PHASE, 0.1, ASSUMED),
+        Prior(SITE, [1.0] * 3, ASSUMED),
+        Prior(LIGHT, 0.05, ASSUMED),
     ]),
     "Bennu today": Case("recon_b", BENNU, [
-        Known(GM, 1e-4, "assumed: two published values differ by 5e-5 (Chesley et al. 2020; JPL)"),
-        Known(J2, 1e-4, ASSUMED),
-        Known(DEC, 0.01, "0.0092 deg between bennu_v15.tpc and v16"),
-        Known(PHASE, 0.065, "W in January 2020 between bennu_v15.tpc and v16"),
-        Known(SITE, [0.2] * 3, ASSUMED),
-        Known(LIGHT, 0.05, ASSUMED),
+        Prior(GM, 1e-4, "assumed: two published values differ by 5e-5 (Chesley et al. 2020; JPL)"),
+        Prior(J2, 1e-4, ASSUMED),
+        Prior(DEC, 0.01, "0.0092 deg between bennu_v15.tpc and v16"),
+        Prior(PHASE, 0.065, "W in January 2020 between bennu_v15.tpc and v16"),
+        Prior(SITE, [0.2] * 3, ASSUMED),
+        Prior(LIGHT, 0.05, ASSUMED),
     ]),
     "Didymos today": Case("didymos", fixed("didymos"), [
-        Known(GM, 1.87, MAKADIA.format("2600 +- 140")),
-        Known("body.companion.gm_m3_s2", 0.0426, MAKADIA.format("1540 +- 220")),
-        Known(J2, 0.012, "radii 394 +- 11 and 290 +- 16 m: Naidu et al. 2024, abstract"),
-        Known("body.companion.mean_anomaly_deg", 2.0, "assumed; unmeasured it grows by 10 deg a year"),
-        Known(SITE, [5.0] * 3, ASSUMED),
-        Known(LIGHT, 0.1, ASSUMED),
+        Prior(GM, 1.87, MAKADIA.format("2600 +- 140")),
+        Prior("body.companion.gm_m3_s2", 0.0426, MAKADIA.format("1540 +- 220")),
+        Prior(J2, 0.012, "radii 394 +- 11 and 290 +- 16 m: Naidu et al. 2024, abstract"),
+        Prior("body.companion.mean_anomaly_deg", 2.0, "assumed; unmeasured it grows by 10 deg a year"),
+        Prior(SITE, [5.0] * 3, ASSUMED),
+        Prior(LIGHT, 0.1, ASSUMED),
     ]),
     "Apophis today": Case("apophis", fixed("apophis"), [
-        Known(GM, 0.5, DIAMETERS),
-        Known(SITE, [6.0] * 3, "assumed: its attitude to 2 deg"),
-        Known(NORMAL, [0.03] * 3, "assumed: its attitude to 2 deg"),
-        Known(LIGHT, 0.1, ASSUMED),
+        Prior(GM, 0.5, DIAMETERS),
+        Prior(SITE, [6.0] * 3, "assumed: its attitude to 2 deg"),
+        Prior(NORMAL, [0.03] * 3, "assumed: its attitude to 2 deg"),
+        Prior(LIGHT, 0.1, ASSUMED),
     ]),
 }  # fmt: skip
 """What was known of each body at a time."""
 POLICIES: Mapping[str, dict[str, Any]] = {"open": {}, "feedback": measured(lead_s=LEAD_S)}
 
 
-def scenario_of(case: str, known: Sequence[Known] = (), policy: str = "open") -> Scenario:
+def scenario_of(case: str, known: Sequence[Prior] = (), policy: str = "open") -> Scenario:
     """The scenario of a case with some of its parameters uncertain."""
     name, changes, _ = CASES[case]
     return load_scenario(name).replace({**changes, **POLICIES[policy], **sigmas(known)})
 
 
-def sigmas(known: Sequence[Known]) -> dict[str, Any]:
+def sigmas(known: Sequence[Prior]) -> dict[str, Any]:
     """Entries of `[knowledge]`."""
     return {f"knowledge.{one.entry}": one.sigma for one in known}
 
@@ -143,7 +143,7 @@ def _planned(scenario: Scenario) -> Plan:
     return plan(scenario, starts=1, certify=True)
 
 
-def kept(found: Plan, known: Sequence[Known]) -> float:
+def kept(found: Plan, known: Sequence[Prior]) -> float:
     """Share of a plan's flights that keep all limits, with parameters that the plan takes as known."""
     mission = found.mission.changed(sigmas(known))
     flown = fly_many(Flyer(mission, found.burns_m_s, seed=SEED), samples=FLIGHTS)

@@ -27,7 +27,7 @@ from scp_recon.reports.pictures import legend, page
 MARKS = "os^DvPX"
 
 
-def looks(*names: str, **more: Any) -> dict[str, Look]:
+def styles(*names: str, **more: Any) -> dict[str, Look]:
     """A marker and a colour for each name, and more that all have."""
     marked = enumerate(zip(names, MARKS, strict=False))
     return {name: {"marker": mark, "color": f"C{i}"} | more for i, (name, mark) in marked}
@@ -42,7 +42,7 @@ FRONTIER: dict[str, Look] = {
     "certified, each node": {"marker": "o", "color": "C0", "ms": 7, "mfc": "none", "ls": ":"},
     "certified, whole flights": {"marker": "D", "color": "C2", "ms": 3, "ls": ":"},
 }
-DRIFTS = looks("missed", "without", "cut short", ls="", ms=5)
+DRIFTS = styles("missed", "without", "cut short", ls="", ms=5)
 PARAMETERS = {
     "body.gm": "GM",
     "body.j2": "J2",
@@ -80,7 +80,7 @@ QUANTITIES = {
 POSITION_M, UNMEASURED_M = 10.0, 1e4
 """Error of the usual measurement, of which `scale` gives multiples, and that which is as good as none,
 m."""
-SOLVERS = looks("CLARABEL", "IPOPT", "QOCO", "SCS", "ECOS", "UNO", ms=6)
+SOLVERS = styles("CLARABEL", "IPOPT", "QOCO", "SCS", "ECOS", "UNO", ms=6)
 WITHIN = {
     "solved": "a plan",
     "within_0_1_of_the_least": "within 10 % of the cheapest",
@@ -144,11 +144,11 @@ def knowledge(tables: list[Table]) -> Figure:
     cases, without = list(plans.case), plans.set_index("case").without
     with page(3.8) as figure:
         lost, price = figure.subplots(1, 2, sharey=True, width_ratios=(1.5, 1.0))
-        for begins, look in looks(*PARAMETERS, ls="", ms=5, mfc="none").items():
+        for begins, look in styles(*PARAMETERS, ls="", ms=5, mfc="none").items():
             own = alone[alone.parameter.str.startswith(begins)]
             share = 100.0 * (without.loc[own.case].to_numpy() - own.kept)
             lost.plot(share, own.case.map(cases.index), label=PARAMETERS[begins], **look)
-        for policy, look in looks("feedback", "open", ls="", ms=5, mfc="none").items():
+        for policy, look in styles("feedback", "open", ls="", ms=5, mfc="none").items():
             percent = plans[f"{policy}_percent"]
             label = OPEN if policy == "open" else policy
             price.plot(percent.clip(lower=0.0), range(len(cases)), label=label, **look)
@@ -342,7 +342,7 @@ def comparison_random(rows: Table) -> Figure:
     places, most = range(len(rows)), rows.solved_by_any.max()
     with page(0.24 * len(rows) + 1.3) as figure:
         left, right = figure.subplots(1, 2, sharey=True, width_ratios=(1.5, 1.0))
-        for column, look in looks(*WITHIN, ls="", ms=6, mfc="none").items():
+        for column, look in styles(*WITHIN, ls="", ms=6, mfc="none").items():
             left.plot(rows[column], places, label=WITHIN[column], **look)
         left.axvline(most, color="0.4", ls="--", lw=1.0, label="solved by any method")
         right.plot(rows.median_processor_s_of_the_solved, places, "ko", ms=5)

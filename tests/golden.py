@@ -220,7 +220,7 @@ def recorded(root: Path, environment: Mapping[str, str], run: str) -> Figures:
     for path in sorted(set(folder.rglob("*")) - before):
         place = TODAY.sub("", str(path.relative_to(folder)).replace(".", "_"))
         if path.is_file():
-            answer |= flat(held(path), place)
+            answer |= flat(content_of(path), place)
     return answer
 
 
@@ -264,7 +264,7 @@ def state_at(nodes: dict[str, Any], at: float) -> str:
     return " ".join(f"{value:.10g}" for value in np.add(planned, [4.0] * 3 + [-3e-4] * 3))
 
 
-def held(path: Path) -> Any:
+def content_of(path: Path) -> Any:
     """What a file holds: of tables the columns, of a plan what its command does not say."""
     if path.name == "solution.json":
         parts = ("scenario", "units", "facets", "nodes")

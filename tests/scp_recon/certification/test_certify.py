@@ -156,7 +156,7 @@ def failures(certified: Plan, told: Solution, checked: Verification) -> list[str
     return inconsistencies(mission, told) + refuted(mission, told, checked.probabilities)
 
 
-def telling(solution: Solution, **changes: Any) -> Solution:
+def stating(solution: Solution, **changes: Any) -> Solution:
     return replace(solution, risk=replace(solution.risk, **changes))
 
 
@@ -170,7 +170,7 @@ def claiming(solution: Solution, **changes: Any) -> Solution:
         of_flights = {"reached": reached, "low": low, "high": high}
         of_flights["at_nodes"] = max(told.at_nodes, reached)
         told = replace(told, **(of_flights | changes))
-    return telling(solution, certificate=told)
+    return stating(solution, certificate=told)
 
 
 def test_certified_solution_is_verified(certified, solution, checked):
@@ -212,7 +212,7 @@ def test_false_strata_are_named(certified, solution, checked, tmp_path):
         {"strata": None},
         {"samples": certified.certificate.samples + 1},
     ):
-        told = telling(solution, certificate=replace(certified.certificate, **lie))
+        told = stating(solution, certificate=replace(certified.certificate, **lie))
         assert "risk" in failures(certified, told, checked)
     read = parse_solution(json.loads(solution.write(tmp_path).read_text("utf-8")), "own")
     assert read.risk == solution.risk
@@ -220,13 +220,13 @@ def test_false_strata_are_named(certified, solution, checked, tmp_path):
 
 def test_uncertified_plan_must_target_the_requirement(certified, solution, checked):
     """The plan of a lower probability does not pass for one of a higher, nor has it converged."""
-    told = telling(solution, certificate=None)
+    told = stating(solution, certificate=None)
     assert failures(certified, told, checked) == []
     asked = solution.risk.target + 1e-6
     higher = certified.mission.scenario.replace({"risk.p_chance": asked})
-    told = replace(telling(told, required=asked), scenario=higher)
+    told = replace(stating(told, required=asked), scenario=higher)
     assert inconsistencies(replace(certified.mission, scenario=higher), told) == ["risk"]
-    missed = telling(solution, target=float(ndtr(ndtri(solution.risk.target) + 0.01)))
+    missed = stating(solution, target=float(ndtr(ndtri(solution.risk.target) + 0.01)))
     assert failures(certified, missed, checked) == ["violation"]
 
 
@@ -238,7 +238,7 @@ def test_wrong_node_probability_is_named(certified, solution, checked, off):
     at = int(np.argmin(least.probability))
     changed = [p + off * (k == at) for k, p in enumerate(least.probability)]
     lie = replace(least, probability=changed, sigma=ndtri(changed).tolist())
-    told = telling(solution, normal_law=[lie if event is least else event for event in law])
+    told = stating(solution, normal_law=[lie if event is least else event for event in law])
     found = failures(certified, replace(told, carried=solution.figures), checked)
     assert "constraints" in found
     assert ("risk" in found) == (solution.risk.scope == "node")
@@ -249,7 +249,7 @@ def test_wrong_node_probability_is_named(certified, solution, checked, off):
 def test_a_flight_law_that_flights_contradict_is_named(certified, solution, checked, told):
     """Of a plan that nothing certifies: 0.3 standard deviations off."""
     law = [replace(solution.risk.normal_law[0], probability=[told], sigma=[float(ndtri(told))])]
-    lie = telling(solution, normal_law=law, certificate=None)
+    lie = stating(solution, normal_law=law, certificate=None)
     assert "risk" in failures(certified, lie, checked)
 
 
@@ -257,7 +257,7 @@ def test_a_flight_law_that_flights_contradict_is_named(certified, solution, chec
 def test_law_of_nodes_contradicts_no_whole_flights(certified, solution):
     """An infeasible plan of whole flights ends with the law of its nodes; a converged one does not."""
     nodes = [replace(solution.risk.normal_law[0], name="emission")]
-    told = telling(solution, normal_law=nodes, certificate=None)
+    told = stating(solution, normal_law=nodes, certificate=None)
     flown = [JointProbability(name=FLIGHT, worst_t_s=0.0, estimate=0.5, low=0.49, high=0.51)]
     ended = replace(told, status=Status.INFEASIBLE.value.name)
     assert refuted(certified.mission, ended, flown) == [f"P({FLIGHT})"]

@@ -132,11 +132,11 @@ SCANNED = 60
 def test_holding_time_matches_a_fine_scan(mission, burns):
     """With burns that make many flights cross limits."""
     bold_burns = burns * np.array([1.03, 0.97, 1.0, 1.0])[:, None]
-    looks = window_samples(mission)
-    coarse = Flyer(mission, bold_burns).fly_block(looks, 0, flights=SCANNED)
-    found = time_held(mission, looks, coarse.states)
-    step, length = 0.5, looks[-1] - looks[0]
-    fine = np.arange(looks[0] + 0.5 * step, looks[-1], step)
+    sampled_s = window_samples(mission)
+    coarse = Flyer(mission, bold_burns).fly_block(sampled_s, 0, flights=SCANNED)
+    found = time_held(mission, sampled_s, coarse.states)
+    step, length = 0.5, sampled_s[-1] - sampled_s[0]
+    fine = np.arange(sampled_s[0] + 0.5 * step, sampled_s[-1], step)
     states = Flyer(mission, bold_burns).fly_block(fine, 0, flights=SCANNED).states
     joint = joint_margins(mission, fine, states[..., :3])
     for name in (*SCIENCE, ALL):
@@ -157,10 +157,10 @@ def test_holding_time_matches_a_fine_scan(mission, burns):
 
 def test_dip_between_two_samples_is_counted(mission):
     """A flight straight through the upper distance limit and back within one spacing."""
-    looks = np.linspace(*mission.schedule.window_s, 58)
-    spacing = looks[1] - looks[0]
+    sampled_s = np.linspace(*mission.schedule.window_s, 58)
+    spacing = sampled_s[1] - sampled_s[0]
     limit = mission.scenario.observation.site_distance_max_m
-    middle = looks[20] + 0.45 * spacing
+    middle = sampled_s[20] + 0.45 * spacing
     curvature, peak = 2e-3, 0.4
 
     def flight(time: np.ndarray) -> np.ndarray:
@@ -173,14 +173,14 @@ def test_dip_between_two_samples_is_counted(mission):
         return track.position + np.maximum(distance, 600.0)[:, None] * sight
 
     step = 1e-2
-    velocity = (flight(looks + step) - flight(looks - step)) / (2 * step)
-    states = np.concatenate([flight(looks), velocity], axis=1)[:, None]
-    margin = joint_margins(mission, looks, states[..., :3])["site_distance"]
+    velocity = (flight(sampled_s + step) - flight(sampled_s - step)) / (2 * step)
+    states = np.concatenate([flight(sampled_s), velocity], axis=1)[:, None]
+    margin = joint_margins(mission, sampled_s, states[..., :3])["site_distance"]
     above = 2.0 * np.sqrt(peak / curvature)
     assert above < spacing
-    assert (margin >= 0.0).sum() >= len(looks) - 1
-    held = time_held(mission, looks, states)["site_distance"].duration[0]
-    assert looks[-1] - looks[0] - held == pytest.approx(above, abs=1.0)
+    assert (margin >= 0.0).sum() >= len(sampled_s) - 1
+    held = time_held(mission, sampled_s, states)["site_distance"].duration[0]
+    assert sampled_s[-1] - sampled_s[0] - held == pytest.approx(above, abs=1.0)
 
 
 @given(samples=st.integers(1, 20_000), share=st.floats(0.0, 1.0))
