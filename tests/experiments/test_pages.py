@@ -108,7 +108,7 @@ def test_a_table_block_is_filled_once(table, shown):
 @pytest.mark.usefixtures("rows")
 def test_a_table_of_no_row_is_refused():
     pages.TABLES.write_text('[plans.plans]\nwhere = "kind=none"\ncolumns = "dv"\n', "utf-8")
-    with pytest.raises(InputError, match=r"plans\.plans: got no row"):
+    with pytest.raises(InputError, match=r"plans\.plans: got"):
         pages.table("plans.plans")
     with pytest.raises(InputError, match="other"):
         pages.table("plans.other")

@@ -108,7 +108,7 @@ def test_unusable_input_names_the_command(folder, tmp_path, bad, capsys):
         read_runs(copy)
     shutil.copy(folder / bad, copy / bad)
     shutil.copy(folder / SURROGATE / "montecarlo.json", copy / PLAN)
-    with pytest.raises(InputError, match=r"flights of plan .*; must be of the plan"):
+    with pytest.raises(InputError, match=r"flights of plan"):
         read_runs(copy)
 
 

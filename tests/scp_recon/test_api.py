@@ -43,7 +43,7 @@ def test_the_example_runs(capsys):
     printed = capsys.readouterr().out
     assert "recon_b, P2: Converged" in printed
     assert "verified: True" in printed
-    assert "farthest from the first (m)" in printed
+    assert "the first (m)" in printed
 
 
 @nightly
@@ -196,7 +196,7 @@ def test_planning_starts_from_files_and_tables(default_plan, tmp_path):
     with pytest.raises(InputError, match=r"shape \(154, 6\).*shape \(n, 7\): t_s, x_m"):
         sr.plan(init=default_plan.states)
     three = sr.load_scenario().replace({"burns.times_s": [0.0, 8000.0, 34842.0]})
-    with pytest.raises(InputError, match=r"^init: got 4 burns; must have 3"):
+    with pytest.raises(InputError, match=r"^init: got 4 burns; .* 3"):
         sr.plan(three, init=default_plan)
 
 
@@ -324,7 +324,7 @@ def test_results_are_frames_of_pandas(default_plan, solution, monkeypatch):
     )
     survey = sr.windows("recon_b", span_days=0.2)
     assert [*survey.to_frame()["opens_s"]] == [window.edges_s[0] for window in survey.windows]
-    with pytest.raises(InputError, match=r"^table: got 'path'; must be one of figures"):
+    with pytest.raises(InputError, match=r"^table: got 'path'; .* figures"):
         flown.to_frame("path")
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(InputError, match=r"scp_recon\[notebooks\]"):
@@ -352,7 +352,7 @@ def test_rounding_counts_as_zero_in_comparisons(name, unit, figure, text):
 def test_flights_are_drawn(default_plan):
     flown = sr.fly(default_plan, samples=200)
     held, lowest = flown.plot(), flown.plot("probability")
-    with pytest.raises(InputError, match=r"^chart: got 'budget'; must be one of held, probability"):
+    with pytest.raises(InputError, match=r"^chart: got 'budget'; .* held, probability"):
         flown.plot("budget")
     for curve, found in zip(held.data, flown.held_s.values(), strict=True):
         assert curve.y[0] == 100.0
@@ -386,7 +386,7 @@ def test_plans_stand_side_by_side(default_plan):
     assert table["p_chance asked of"] == ("every node", None)
     assert "total delta-v" in table._repr_html_()
     assert repr(table) == str(table)
-    with pytest.raises(KeyError, match=r"'delta-v'; .*there are scenario, .*total delta-v"):
+    with pytest.raises(KeyError, match=r"'delta-v'; .* scenario, .*total delta-v"):
         table["delta-v"]
 
 
@@ -438,5 +438,5 @@ def test_a_campaign_gives_a_table_and_figures(tmp_path):
     again, _ = sr.campaign(study, tmp_path, workers=0)
     assert again.equals(table)
     assert sr.read_campaign(str(tmp_path)).equals(table)
-    with pytest.raises(InputError, match="without rows; must hold a campaign"):
+    with pytest.raises(InputError, match="without rows"):
         sr.read_campaign(str(tmp_path / "none"))

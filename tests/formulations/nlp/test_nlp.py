@@ -474,5 +474,5 @@ def test_ipopt_finds_the_same_plan_with_parameters(known):
 )
 def test_other_programs_refuse_parameters(variant, changes):
     mission = mission_with(**changes)
-    with pytest.raises(InputError, match=r"shooting' if no force depends on time, without drifts"):
+    with pytest.raises(InputError, match=r"shooting' if no force"):
         ipopt.plan(mission, initial_guess.cold(mission), variant=variant)

@@ -142,7 +142,7 @@ def test_a_number_in_a_sum_is_refused():
     z, numbers = cp.Variable(2), Numbers()
     sums = numbers.array("one", 2) + numbers.array("other", 2)
     program = cp.Problem(cp.Minimize(cp.sum(z)), [z >= sums])
-    with pytest.raises(ValueError, match="does not stand alone"):
+    with pytest.raises(ValueError, match="stand alone"):
         CompiledProgram(Model(program, z, {}, numbers))
 
 
@@ -153,7 +153,7 @@ def test_a_program_that_is_not_disciplined_is_refused():
     assert products.is_dcp()
     concave = cp.Problem(cp.Minimize(-cp.norm(burns)), [burns <= one * 1.0, other * burns <= one])
     for program in (products, concave):
-        with pytest.raises(ValueError, match="not disciplined convex in its parameters"):
+        with pytest.raises(ValueError, match="disciplined convex"):
             CompiledProgram(Model(program, burns, parameters))
 
 

@@ -67,7 +67,7 @@ def test_dynamics_without_finite_derivatives_are_refused(formulation, solver):
     subproblem = make_subproblem(lin.problem, every_row(lin, "P3", 4), formulation, solver)
     with (
         np.errstate(invalid="ignore"),
-        pytest.raises(SubproblemError, match="no finite derivatives at the iterate"),
+        pytest.raises(SubproblemError, match="finite derivatives"),
     ):
         subproblem.update(broken)
 

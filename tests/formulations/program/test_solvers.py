@@ -364,7 +364,7 @@ def test_a_solver_asked_to_be_compared_stands_alone(status, monkeypatch):
     solver, made = FallbackSolver("FAKE"), []
     monkeypatch.setattr(solvers, "ByCvxpy", lambda *given: made.append(given))
     if status == cp.INFEASIBLE:
-        with pytest.raises(ValueError, match="FAKE ended with status"):
+        with pytest.raises(ValueError, match="FAKE ended"):
             solver.solve(program)
     else:
         assert not solver.solve(program).accurate

@@ -55,7 +55,7 @@ def test_the_page_shows_the_plan_of_its_sliders(server, tmp_path):
 
         page.evaluate(MOVE, ["burns.times_s.1", 12_000])
         page.wait_for_function("explorer.state() === 'refused'")
-        assert "this burn may be between" in page.inner_text("#reason")
+        assert "may be between" in page.inner_text("#reason")
         assert page.evaluate("document.body.classList.contains('stale')")
         assert page.is_disabled("#save")
         assert page.evaluate(MOVE, ["risk.p_chance", 2])[0] == "refused"  # without the server

@@ -77,4 +77,4 @@ def test_wrong_spin_of_known_body_is_named():
     overrides = "observation.window_s=[13200, 16500]", "body.prime_meridian_rate_deg_day=1600.0"
     said = refusal("recon_b", *overrides)
     assert said.startswith("observation.window_s: got ")
-    assert "body.prime_meridian_rate_deg_day: got 1600; Bennu has 2011" in said
+    assert "_deg_day: got 1600; Bennu has 2011" in said

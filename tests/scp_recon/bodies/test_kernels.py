@@ -74,7 +74,7 @@ def test_dsk_of_other_or_several_shapes_refused(tmp_path, spice):
     assert len(read_dsk(one, ROCK_ID)[1]) == len(ROCK.facets)
     with pytest.raises(InputError, match=f"must be of body {ROCK_ID + 1}"):
         read_dsk(one, ROCK_ID + 1)
-    with pytest.raises(InputError, match="of several segments; must hold one shape alone"):
+    with pytest.raises(InputError, match="of several segments"):
         read_dsk(write_dsk(tmp_path / "two.bds", ROCK, spice, segments=2), ROCK_ID)
 
 

@@ -282,7 +282,7 @@ def test_too_many_flights_are_refused():
         flights_needed(1.0 - 1e-7)
     assert error.value.entry == "risk.p_chance"
     assert error.value.given == "0.9999999"
-    assert "at most 0.9997, or certify=False" in error.value.allowed
+    assert "at most 0.9997" in error.value.allowed
     assert flights_needed(0.9997) == 1_000_000
 
 

@@ -114,6 +114,6 @@ def test_what_is_left_is_shown_in_every_step(monkeypatch):
             count(SimpleNamespace(step=step, expected=expected, result=result))
         clock[0] = 500.0
         count(SimpleNamespace(step="exact", expected=None, result=result))
-    assert "of 2, about 10 s left, then descents" in shown[0]
+    assert "of 2, about 10 s left" in shown[0]
     assert shown[2].endswith("; about 50 s left, then its plan")
     assert "left" not in shown[3]

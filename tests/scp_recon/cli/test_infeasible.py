@@ -181,7 +181,7 @@ def test_nothing_is_proposed_that_does_not_verify(small_burns, monkeypatch):
     assert found.remedies == ()
     assert {SIZE, CORRECTED, PROBABILITY} <= set(found.tried)
     words = "\n".join(advice_on(found, case.failed))
-    assert "no values were found" in words
+    assert "no values" in words
     assert "with: " not in words
 
 
@@ -194,7 +194,7 @@ def test_diagnosis_ends_with_its_time(small_burns, monkeypatch):
     assert process_time() - began < 3.0
     assert found.limit_s == pytest.approx(0.3)
     assert {CORRECTED, PROBABILITY} <= set(found.left_out)
-    assert "after 0 s of the processor" in advice_on(found, case.failed)[-1]
+    assert "after 0 s" in advice_on(found, case.failed)[-1]
 
 
 def test_feedback_is_tried_with_what_it_needs(small_burns, monkeypatch):
@@ -257,7 +257,7 @@ def test_too_small_burns_bind_without_uncertainty_too(monkeypatch):
     assert found.without_uncertainty is Status.INFEASIBLE
     assert [one.name for one in found.remedies] == [SIZE]
     words = "\n".join(advice_on(found, case.failed))
-    assert "no lower probability helps" in words
+    assert "no lower probability" in words
     assert not {PROBABILITY, CORRECTED} & {*found.tried, *found.left_out}
 
 

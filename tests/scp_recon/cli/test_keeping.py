@@ -122,7 +122,7 @@ def test_run_without_out_makes_its_own_folder(tmp_path, monkeypatch, capsys):
     assert compare.main(["runs/latest", str(mine)]) == 0
     assert capsys.readouterr().err == ""
     assert solve.main(["--out", "runs/latest"]) == 2
-    assert "points to the last finished run" in capsys.readouterr().err
+    assert "last finished run" in capsys.readouterr().err
 
 
 STRANGE = "observation.emission_min_deg=0.349"

@@ -72,7 +72,7 @@ def test_infeasible_draft_proposes_nothing_untried(monkeypatch, capsys):
     written = Path("mine.toml").read_text("utf-8")
     assert f"status: {Cause.STATUS.value}" in said
     assert f"# status: {Cause.STATUS.value}" in written
-    assert "no remedy was tried; the command above tries some" in written
+    assert "no remedy was tried" in written
     assert "To change" not in written
     assert tomllib.loads(written)["name"] == "mine"
 
@@ -100,7 +100,7 @@ def test_draft_is_not_planned_where_unwritable(capsys, monkeypatch):
     Path("mine.toml").write_text("mine", "utf-8")
     monkeypatch.setattr(drafts, "_planned", lambda _: pytest.fail("planned"))
     assert run("mine.toml/below", *BENNU) == 2
-    assert "must be a folder to write to" in capsys.readouterr().err
+    assert "must be a folder" in capsys.readouterr().err
     assert run("mine", *BENNU) == run("mine.toml", *BENNU) == 2
-    assert "must not exist yet" in capsys.readouterr().err
+    assert "must not exist" in capsys.readouterr().err
     assert Path("mine.toml").read_text("utf-8") == "mine"

@@ -171,7 +171,7 @@ def test_kernel_in_metres_is_named_with_its_unit(export, tmp_path, capsys):
     )
     said = capsys.readouterr().err
     assert f"error: --from-spice {meta}, at --from: got 11" in said
-    assert "must be in km and km/s, not m and m/s?" in said
+    assert "must be in km" in said
 
 
 SPICE = ("--from-spice", "META", "--spacecraft=-64")

@@ -155,7 +155,7 @@ def test_every_writer_refuses_what_it_did_not_write(line, tmp_path, solution, ca
         path.write_text("the user's", "utf-8")
         capsys.readouterr()
         assert main(words) == 2
-        assert "which holds something else" in capsys.readouterr().err
+        assert "holds something else" in capsys.readouterr().err
         assert path.read_text("utf-8") == "the user's"
         path.write_bytes(kept)
 
@@ -163,7 +163,7 @@ def test_every_writer_refuses_what_it_did_not_write(line, tmp_path, solution, ca
 def test_own_notes_beside_plans_are_kept(tmp_path, solution, default_plan):
     """Notes under the names of an unverified plan, of old results, and of the latest run."""
     (tmp_path / "solution_unverified.json").write_text("mine", "utf-8")
-    with pytest.raises(InputError, match="which holds something else"):
+    with pytest.raises(InputError, match="holds something else"):
         sr.save(default_plan, tmp_path)
     assert (tmp_path / "solution_unverified.json").read_text("utf-8") == "mine"
     folder = tmp_path / "plan"
@@ -211,7 +211,7 @@ def test_pipe_is_read_until_its_writer_ends(tmp_path, monkeypatch):
     writer = os.open(pipe, os.O_RDWR)
     for begun in (b"", b"name = "):
         os.write(writer, begun)
-        with pytest.raises(InputError, match=r"a pipe into which nothing is written for 0\.1 s"):
+        with pytest.raises(InputError, match=r"0\.1 s"):
             read_text(pipe, "scenario", "text")
     monkeypatch.undo()
     os.write(writer, b"name = ")

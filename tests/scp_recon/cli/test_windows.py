@@ -52,4 +52,4 @@ def test_a_site_without_windows_says_so(tmp_path, capsys):
     assert run(str(dark), "--chart", str(tmp_path / "dark.png")) == 0
     assert "no whole window" in capsys.readouterr().out
     assert run(str(always)) == 0
-    assert "the limits hold throughout" in capsys.readouterr().out
+    assert "hold throughout" in capsys.readouterr().out

@@ -118,7 +118,7 @@ def test_certified_plan_reaches_its_probability_in_flight(erring):
     assert 0.9 < plan.certificate.reached < 0.92  # and no more than sampling explains
     assert plan.target > 0.9
     assert plan.cost > aimed.cost
-    with pytest.raises(InputError, match="must be node or flight"):
+    with pytest.raises(InputError, match="node or flight"):
         replace(own, scope="uniform").certify()
 
 
@@ -305,7 +305,7 @@ def test_a_plan_tells_what_it_is(problem):
     with pytest.raises(InputError, match=r"guess: got shape \(3, 6\)"):
         problem.solve(np.zeros((3, 6)))
     closed = replace(problem, initial_covariance=COVARIANCE, **corrected([1], [8]))
-    with pytest.raises(InputError, match="feedback: got corrected burns; goes with the formul"):
+    with pytest.raises(InputError, match="feedback: got corrected burns"):
         closed.solve(formulation="frozen-stm")
 
 
@@ -391,5 +391,5 @@ def test_bad_covariances_of_parameters_are_named(problem, flow):
     ):
         with pytest.raises(InputError, match=words):
             replace(problem, parameter_covariance=covariance)
-    with pytest.raises(InputError, match="goes with an ExpressionFlow"):
+    with pytest.raises(InputError, match="an ExpressionFlow"):
         replace(problem, flow=Off(flow, lambda a: a), parameter_covariance=PARAMETERS)

@@ -49,7 +49,7 @@ def test_a_missed_burn_leaves_the_free_drift(export):
     flown = integrate(mission.forces, drift.states[0], ends)[-1]
     np.testing.assert_allclose(drift.states[-1, :3], flown[:3], atol=0.01)
     text = csv_text(drifting)
-    assert "burn 2: missed; a free drift" in text
+    assert "burn 2: missed" in text
     assert "# 1 burns, impulses" in text
     assert "MAN_EPOCH" in opm_text(drifting)
     assert opm_text(drifting).count("MAN_EPOCH") == 1
@@ -99,7 +99,7 @@ def test_nodes_off_the_burns_path_are_refused(solution):
     states = [list(state) for state in solution.nodes.state]
     states[40][1] += 0.02
     nodes = replace(solution.nodes, state=states)
-    with pytest.raises(InputError, match="off the path that its burns give"):
+    with pytest.raises(InputError, match="off the path"):
         fly_coasts(replace(solution, nodes=nodes))
 
 

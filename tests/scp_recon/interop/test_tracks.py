@@ -165,7 +165,7 @@ def test_segments_meet_at_burns_in_order():
     times = oem_track(path, "Didymos").times_s
     assert times.tolist() == [0.0, 3600.0, 7200.0, 7200.0, 9000.0, 10_800.0]
     early = again.replace("T02:", "T01:")
-    with pytest.raises(InputError, match="later than the state before") as caught:
+    with pytest.raises(InputError, match="later than") as caught:
         oem_track(hera(("COVARIANCE_START", f"{early}COVARIANCE_START")), "Didymos")
     assert caught.value.entry.endswith("line 30")
 
@@ -176,7 +176,7 @@ def test_segments_meet_at_burns_in_order():
 def test_oem_about_a_barycentre_is_doubted(body, doubted):
     path = hera()
     if doubted is None:
-        with pytest.raises(InputError, match="got DidymosBarycenter; must be 65803") as caught:
+        with pytest.raises(InputError, match=r"got DidymosBarycenter; .* 65803") as caught:
             oem_track(path, body)
         assert caught.value.entry.endswith("CENTER_NAME, line 8")
         return
@@ -206,7 +206,7 @@ def test_wrong_curvature_of_a_track_is_doubted(export, track):
         replace(track, states=turned.reshape(-1, 6)),
     ):
         (doubt,) = pull_doubts(export.mission, wrong)
-        assert "from that by Bennu and sunlight" in str(doubt)
+        assert "by Bennu and sunlight" in str(doubt)
 
 
 def test_utc_epoch_of_a_tdb_table_is_refused(export):

@@ -126,7 +126,7 @@ def test_absent_scheduler_is_an_input_error_without_traceback(monkeypatch):
         raise TimeoutError  # which says nothing
 
     monkeypatch.setattr(distributed, "Client", lost)
-    with pytest.raises(InputError, match=r"where none answers \(TimeoutError\)"):
+    with pytest.raises(InputError, match=r"none answers"):
         list(Cluster("tcp://127.0.0.1:9", LIMITS)(Quick(), some_jobs(1)))
     assert (heard, log.isEnabledFor(logging.CRITICAL)) == ([False], True)
 
@@ -138,7 +138,7 @@ def test_worker_of_other_versions_is_unfit():
 
 @pytest.mark.parametrize("address", ["foo", "", "tcp://127.0.0.1:x"])
 def test_bad_address_is_refused(tmp_path, address):
-    with pytest.raises(InputError, match="must be the address of a Dask scheduler"):
+    with pytest.raises(InputError, match="a Dask scheduler"):
         run_all(Quick(), some_jobs(2), tmp_path / "a", Cluster(address, LIMITS))
 
 

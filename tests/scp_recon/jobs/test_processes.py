@@ -70,13 +70,9 @@ def test_what_does_not_pickle_is_a_message():
     odd, dead, whole = in_order(
         Processes(1, LIMITS), Naughty(ways=((0, "raise oddly"), (1, "die"))), some_jobs(3)
     )
-    with pytest.raises(
-        InputError, match="job 0, failed: OddError: 1 and 2; every job must end with a result"
-    ):
+    with pytest.raises(InputError, match="OddError: 1 and 2"):
         odd.result()
-    with pytest.raises(
-        InputError, match="flights: got block 1, died: ended its process in each of 3"
-    ):
+    with pytest.raises(InputError, match="got block 1, died"):
         dead.result("flights", "block")
     assert whole.result() == Quick()(2)
     with pytest.raises(OddError):

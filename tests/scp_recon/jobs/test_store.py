@@ -123,7 +123,7 @@ def test_full_disk_stops_and_the_run_continues(tmp_path):
     jobs, unlimited = some_jobs(50), resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (2_000, unlimited[1]))
     try:
-        with pytest.raises(InputError, match=r"file too large.*run the same command to continue"):
+        with pytest.raises(InputError, match=r"file too large"):
             run_all(Quick(), jobs, tmp_path / "a")
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, unlimited)
@@ -143,16 +143,16 @@ def test_a_row_has_its_files_before_it(tmp_path, monkeypatch):
 
     full = raising(OSError(errno.ENOSPC, "No space left on device"))
     monkeypatch.setattr(module, "write_atomically", full)
-    with pytest.raises(InputError, match="no space left on device"):
+    with pytest.raises(InputError, match="no space left"):
         run_all(Quick(), some_jobs(2), tmp_path)
     assert [key for key, _ in read_rows(tmp_path / "rows.jsonl")] == [0]
 
 
 def test_unusable_path_is_refused_and_leaves_no_lock(tmp_path):
     (tmp_path / "rows.jsonl").mkdir()
-    with pytest.raises(InputError, match=r"rows.jsonl.* must be a folder to write to"):
+    with pytest.raises(InputError, match=r"rows.jsonl.* must be a folder"):
         Store(tmp_path / "rows.jsonl", DEPENDS_ON)
     assert [path.name for path in tmp_path.iterdir()] == ["rows.jsonl"]
     (tmp_path / "file").touch()
-    with pytest.raises(InputError, match=r"out: .* must be a folder to write to"):
+    with pytest.raises(InputError, match=r"out: .* must be a folder"):
         Store(tmp_path / "file" / "rows.jsonl", DEPENDS_ON)

@@ -145,7 +145,7 @@ def test_flights_miss_a_burn_on_request():
     assert found.model_copy(update={"drift": None}) == plain
     gates = sr.fly(plan, 200, miss=2, errors="gates").drift
     assert gates.closest_m != found.drift.closest_m  # drifts begin with the errors that were flown
-    with pytest.raises(InputError, match=r"miss: got 5; must be .* 1 to 4"):
+    with pytest.raises(InputError, match=r"miss: got 5; .* 1 to 4"):
         sr.fly(plan, 200, miss=5)
 
 

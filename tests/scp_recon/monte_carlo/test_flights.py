@@ -198,7 +198,7 @@ def test_stopped_or_few_flights_are_not_narrowed(config, monkeypatch):
 
 
 def test_failed_block_is_named(config):
-    with pytest.raises(InputError, match="block 2, died: of hunger"):
+    with pytest.raises(InputError, match="block 2, died"):
         fly_many(config, samples=SAMPLES, executor=failing)
 
 

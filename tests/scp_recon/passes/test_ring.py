@@ -148,9 +148,9 @@ def test_bad_files_are_told_by_the_entry(tmp_path):
         spaces_of(from_file(other))
     with pytest.raises(InputError, match=r"boundary\.home\.spacecraft_id: got nothing"):
         spaces_of(from_file(tmp_path / "home.bsp"))
-    with pytest.raises(InputError, match=r"boundary\.home.*flown must be left out"):
+    with pytest.raises(InputError, match=r"boundary\.home.*flown"):
         from_file(tmp_path / "home.csv", flown=True)
-    with pytest.raises(InputError, match=r"boundary\.home.*spacecraft_id must be left out"):
+    with pytest.raises(InputError, match=r"boundary\.home.*spacecraft_id"):
         home_scenario(spacecraft_id=-64)
 
 

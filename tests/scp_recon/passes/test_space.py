@@ -93,7 +93,7 @@ def test_states_and_home_orbit_replace_each_other():
     assert speeds[1] == pytest.approx(2.0 * speeds[0], rel=1e-12)
     home = {"radius_m": 1000.0, "normal": [1.0, 0.0, 0.0]}
     both = {"home": home, "initial_position_m": [0.0, 900.0, 0.0]}
-    with pytest.raises(InputError, match=r"left out beside boundary.home"):
+    with pytest.raises(InputError, match=r"beside boundary.home"):
         validate_scenario({"base": "recon_b", "boundary": both})
 
 

@@ -357,7 +357,7 @@ def test_starts_end_by_the_rule():
         < 0.01
         < replace(without, optima=(replace(least, starts=(*range(14),)),)).chance
     )
-    assert "0 optima of P3, 1 minimum of its violation" in str(without)
+    assert "0 optima of P3, 1 minimum" in str(without)
     made = sr.plan(problem="P3", starts="auto", overrides=[COARSE])
     assert made.starts.number == 12
     assert made.starts.chance < 0.05

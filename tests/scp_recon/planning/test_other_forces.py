@@ -184,7 +184,7 @@ def test_missing_degrees_of_the_field_are_refused(overrides, given, tmp_path):
 def test_forces_that_turn_need_a_time():
     turning = mission_of(f"{DEGREE}=2")
     state = turning.initial_state
-    with pytest.raises(ValueError, match="times at which arcs start"):
+    with pytest.raises(ValueError, match="arcs start"):
         propagate(state, 1.0, turning.forces)
     with pytest.raises(ValueError, match="surroundings"):
         accelerations(state[:3, None], turning.forces)

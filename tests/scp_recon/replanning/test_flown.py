@@ -173,7 +173,7 @@ def test_corrected_plan_continues_from_its_cut_off(corrected):
     assert [one.burn for one in made.policy.corrections] == [3, 4]
     assert again.parent.commanded_m_s == pytest.approx(flown.commanded(state, 4_400.0))
     assert made.by_policy is not None
-    assert "the policy of a solution alone would command burn 2 at 8000 s as" in made.by_policy
+    assert "command burn 2 at 8000 s" in made.by_policy
     assert FlownPlan.of(made).failed == ()
 
 
@@ -274,14 +274,14 @@ def test_a_covariance_has_axes_of_its_own(default_plan, state):
     plan = sr.replan(default_plan, AT, state, radial, covariance_frame="rtn")
     axis = state[:3] / np.linalg.norm(state[:3])
     assert plan.covariances[0, :3, :3] == pytest.approx(100.0 * np.outer(axis, axis), abs=1e-6)
-    with pytest.raises(InputError, match=r"^at_s: .*must not be before 17000 s"):
+    with pytest.raises(InputError, match=r"^at_s: .*before 17000 s"):
         sr.replan(plan, 16_000.0, state)
 
 
 def test_only_exact_risk_with_uncertainty_is_certified(default_plan, mission, state):
     exact = ["risk.allocation=exact"]
     p3_plan = Planner(mission).plan(initial_guess.cold(mission), problem="P3")
-    with pytest.raises(InputError, match=r"^certify: got False; goes with problem='P2'"):
+    with pytest.raises(InputError, match=r"^certify: got False; .*problem='P2'"):
         sr.replan(p3_plan, AT, state, overrides=exact, certify=False)
     plan = sr.replan(default_plan, AT, state, overrides=exact, certify=False)
     assert plan.certificate is None
@@ -309,5 +309,5 @@ def test_doubtful_file_is_told_other_grid_refused(solution, verification, state)
     (warning,) = mission_left(found, Delivery(AT, state)).warnings
     assert "not verified: safety_radius" in str(warning)
     finer = solution.scenario.replace({"grid.step_max_s": 200.0})
-    with pytest.raises(InputError, match=r"^plan: got nodes.t_s that contradict"):
+    with pytest.raises(InputError, match=r"^plan: got nodes.t_s"):
         FlownPlan.of(replace(solution, scenario=finer))

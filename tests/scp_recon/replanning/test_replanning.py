@@ -124,7 +124,7 @@ def test_one_burn_meets_velocity_not_position(late):
     assert missed.velocity_m_s < 1e-8
     with pytest.raises(InputError, match="needs two burns"):
         initial_guess.ballistic(mission)
-    with pytest.raises(InputError, match=r"algorithm.*must be scvx or ptr"):
+    with pytest.raises(InputError, match=r"algorithm.*scvx or ptr"):
         Planner(mission, algorithm="scvx-star")  # which cannot weigh a miss
     assert [letter for letter, _ in other_starts(mission)] == ["c", "d"]
     assert late.burns_m_s[0] == pytest.approx(mission.final_state[3:] - end[3:], abs=1e-7)
@@ -182,7 +182,7 @@ def test_burns_may_be_added_or_left_out(flown, at_s, off, times):
     assert verify(plan.mission, make_solution(plan)).ok
     anew = sr.plan(plan.mission.scenario)
     assert plan.total_dv_m_s == pytest.approx(anew.total_dv_m_s, rel=1e-5)
-    with pytest.raises(InputError, match=r"^burns.times_s: .*must keep"):
+    with pytest.raises(InputError, match=r"^burns.times_s: .*keep"):
         again(flown, 26_000.0, OFF, "burns.times_s=[0, 8100, 25000, 34842]")
 
 
@@ -192,7 +192,7 @@ def test_burns_added_after_the_last_one_go_home(flown):
     assert plan.status is Status.CONVERGED
     assert verify(plan.mission, make_solution(plan)).ok
     assert "burns.times_s" not in [one.entry for one in plan.mission.warnings]
-    with pytest.raises(InputError, match=r"^at_s: .*later burns added to burns.times_s"):
+    with pytest.raises(InputError, match=r"^at_s: .*burns.times_s"):
         again(flown, 38_000.0, OFF)
 
 
@@ -352,7 +352,7 @@ def test_the_last_burn_may_come_later(default_plan, flown):
     given = after_missed_burn(flown, 9_000.0)
     left = sr.replan(default_plan, **given, goal="return", arrive_by=38_000.0)
     assert left.mission.scenario.burns.times_s[-1] == 38_000.0
-    with pytest.raises(InputError, match=r"arrive_by: got 20000 s; must be after .* 25000 s"):
+    with pytest.raises(InputError, match=r"arrive_by: got 20000 s; .* 25000 s"):
         sr.replan(default_plan, **given, arrive_by=20_000.0)
     with pytest.raises(InputError, match="goal: got 'home'"):
         sr.replan(default_plan, **given, goal="home")

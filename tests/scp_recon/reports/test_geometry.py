@@ -157,7 +157,7 @@ def test_missing_shape_file_is_named(solution, tmp_path):
     scenario = solution.scenario.model_copy(update={"body": body})
     assert shape_of(scenario).description == "shape file of 8 facets"
     file.unlink()
-    assert "cannot be read here" in shape_of(scenario).description
+    assert "cannot be read" in shape_of(scenario).description
     bare = body.model_copy(update={"shape_file": None, "radii_m": None})
     assert "through the site" in shape_of(scenario.model_copy(update={"body": bare})).description
 

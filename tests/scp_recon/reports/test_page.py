@@ -199,7 +199,7 @@ def test_command_writes_out_or_refuses(plan_folder, tmp_path, monkeypatch, capsy
     assert report.main([str(plan_folder), *camera, "--out", "new/page.html"]) == 0
     assert f"written: {Path('new/page.html')}" in capsys.readouterr().out
     page = Path("new/page.html").read_text("utf-8")
-    assert "camera of 10 deg and 512 pixels across" in page
+    assert "10 deg and 512 pixels" in page
 
 
 def elsewhere(solution: Solution, table: str, **entries: Any) -> Solution:
@@ -305,7 +305,7 @@ def test_solve_writes_the_report_beside_the_plan(tmp_path, monkeypatch):
     assert (tmp_path / "report.html").read_text("utf-8") == page
     other = (tmp_path / "report_unverified.html").read_text("utf-8")
     assert "<strong>not verified: status" in other
-    assert "violated by up to" in other
+    assert "violated by" in other
 
 
 IN_THE_WINDOW, AFTER_IT = 15_000.0, 17_000.0

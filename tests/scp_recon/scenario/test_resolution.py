@@ -207,7 +207,7 @@ def test_a_normal_radius_in_another_unit_is_refused(radius_m, tmp_path):
     assert rock(body=body, site=PLACE | {"normal_radius_m": 30.0}).site.normal_radius_m == 30.0
     error = refused(body=body, site=PLACE | {"normal_radius_m": radius_m})
     assert error.entry == "site.normal_radius_m"
-    assert "from a tenth of a facet" in error.allowed
+    assert "a tenth of" in error.allowed
 
 
 @pytest.mark.parametrize(
@@ -301,7 +301,7 @@ def test_wrong_or_unknown_epochs_are_refused(epoch, words):
 def test_another_epoch_inherits_no_sun():
     error = refused("epoch.tdb=2021-01-01T00:00:00", "body.prime_meridian_at_epoch_deg=3.0")
     assert error.entry == "sun.body_position_km"
-    assert "Another epoch inherits no Sun" in error.allowed
+    assert "inherits no Sun" in error.allowed
 
 
 def test_an_epoch_changed_alone_is_refused(scenario):
@@ -354,7 +354,7 @@ def test_stored_field_must_agree_with_j2():
     j2 = math.sqrt(5.0) * 0.0192 / 4.0
     found = rock(body=body | {"j2": j2})
     assert found.replace({"risk.p_chance": 0.8}).body == found.body
-    with pytest.raises(InputError, match=r"body\.j2: got 0\.04; must agree with 0\.0107"):
+    with pytest.raises(InputError, match=r"body\.j2: got 0\.04; .* 0\.0107"):
         found.replace({"body.j2": 0.04})
 
 
