@@ -205,7 +205,7 @@ ASKED_OF_POLICIES = (0.7, 0.9, 0.99)
 POLICY_ERRORS, POLICY_ERRORS_AT = (0.1, 10.0), 0.99
 """Times the usual error of the measurement, and the probability at which it varies."""
 POLICY_FLIGHTS: Mapping[PolicyKind, int] = {"open": 10_000, "feedback": 10_000, "replan": 370}
-"""Of a plan. The 99 % quantile of delta-v has an interval from 368 flights on."""
+"""Flights by each policy. The 99 % quantile of delta-v has an interval from 368 flights on."""
 
 
 class Case(NamedTuple):

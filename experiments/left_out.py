@@ -321,7 +321,7 @@ SETS: dict[str, tuple[str, tuple[str, ...], Callable[[Errors], str]]] = {
 }  # fmt: skip
 """Sources that err together, in the order of the table: label, members, their 1 sigma in words."""
 PATH_SETS = (INITIAL, CHEMICAL, "path")
-"""Those that are flown in the planner's dynamics; the others are flown by the whole spacecraft."""
+"""Sources that are flown in the planner's dynamics; the others are flown by the whole spacecraft."""
 POSITION = ("x_m", "y_m", "z_m")
 
 

@@ -69,7 +69,7 @@ SUMMED: Mapping[str, tuple[str, Callable[[Case], str]] | None] = {
     "reconnaissance_map": ("latitudes", latitude),
     "ryugu_map": ("ryugu_latitudes", latitude),
 }
-"""Of each campaign the name of its summary, and what it is summed up by."""
+"""Name of each campaign's summary, and the function that sums it up."""
 
 
 def feasible(cases: pd.DataFrame) -> pd.Series:

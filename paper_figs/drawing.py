@@ -22,7 +22,7 @@ Look = dict[str, Any]
 
 BURN = "C1"
 BEYOND_PT = 5.0
-"""Of words from the point that they name."""
+"""Distance of words from the point that they name."""
 
 
 def history(axes: Axes, shown: History, when: tuple[float, float]) -> None:

@@ -91,7 +91,7 @@ def _warm() -> None:
 
 
 def summary(rows: Sequence[Record]) -> list[Record]:
-    """Of the scenarios that anything solves: how many the default solves, how near, in what time."""
+    """Sum up scenarios that anything solves: how many the default solves, how near, in what time."""
     found = pd.DataFrame(rows)
     found["over"] = found.total_dv_m_s / found.least_m_s - 1.0
     found["simple_over"] = found.simple_m_s / found.least_m_s - 1.0

@@ -48,11 +48,11 @@ class OuterRows(ca.Callback):
         self.construct("outer", {})
 
     def get_sparsity_in(self, _: int) -> ca.Sparsity:
-        """Of the burns."""
+        """Sparsity of the burns."""
         return ca.Sparsity.dense(*self._shape)
 
     def get_sparsity_out(self, _: int) -> ca.Sparsity:
-        """Of the values."""
+        """Sparsity of the values."""
         return ca.Sparsity.dense(self.count, 1)
 
     def at(self, burns: ca.DM) -> tuple[Array, Array]:
@@ -88,12 +88,12 @@ class _Slopes(ca.Callback):
         return 2
 
     def get_sparsity_in(self, number: int) -> ca.Sparsity:
-        """Of the burns, and of the values."""
+        """Sparsity of the burns, and of the values."""
         count, unknowns = self._size
         return ca.Sparsity.dense(count, 1) if number else ca.Sparsity.dense(3, unknowns // 3)
 
     def get_sparsity_out(self, _: int) -> ca.Sparsity:
-        """Of the derivatives."""
+        """Sparsity of the derivatives."""
         return ca.Sparsity.dense(*self._size)
 
     def eval(self, arguments: Sequence[ca.DM]) -> list[Any]:

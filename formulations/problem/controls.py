@@ -28,7 +28,7 @@ import numpy as np
 from formulations.arrays import Array, Indices
 
 Cost = Literal["nominal", "expected", "dv99"]
-"""Of the burns' sizes summed: the plan's own, the mean, or the 99 % quantile."""
+"""Kinds of cost by the sum of the burns' sizes: the plan's own, the mean, the 99 % quantile."""
 
 
 @dataclass(frozen=True, eq=False)

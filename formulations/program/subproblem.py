@@ -32,7 +32,7 @@ from formulations.rows.cones import Margins, Rows
 Penalty = Literal["exact", "proximal", "augmented", "least", "bounded"]
 
 DYNAMICS_WEIGHT = 10.0
-"""Of the dynamics against a constraint, so that infeasible cases violate constraints, not physics."""
+"""Weight of the dynamics over constraints, so that infeasible cases violate those, not physics."""
 
 
 @dataclass(frozen=True)

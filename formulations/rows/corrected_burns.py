@@ -56,7 +56,7 @@ class Level(NamedTuple):
 
 
 LevelAt = Callable[[Array, Array, Array], Level]
-"""Of velocities (n, 3), factors (n, 3, c) and x (n,)."""
+"""Makes the level at velocities (n, 3), factors (n, 3, c) and x (n,)."""
 
 
 class CorrectedBurns:

@@ -218,7 +218,7 @@ class Case:
 
     @property
     def scenario(self) -> Scenario:
-        """That of the failed plan."""
+        """The failed plan's scenario."""
         return self.failed.mission.scenario
 
     def rough(self, changes: Changes) -> Plan | None:

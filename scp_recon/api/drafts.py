@@ -56,7 +56,7 @@ BOUNDARY_AT = {"initial": (0, "at --from"), "final": (-1, "at --to")}
 METRES = {"km": 1e3, "m": 1.0, "mm": 1e-3}
 """Units of positions that files may have, m."""
 HEAD_COLUMNS = 98
-"""Of the head of a scenario's file."""
+"""Width of the head of a scenario's file."""
 
 
 @dataclass(frozen=True)

@@ -38,7 +38,7 @@ from scp_recon.scenario.schema import Scenario
 METHODS = ("scp", "ipopt")
 OBJECTIVES = ("delta-v", "probability")
 VARIANT = "tuned"
-"""Of the nonlinear program, unless another is chosen."""
+"""Variant of the nonlinear program, unless another is chosen."""
 BUDGET_MIN_M_S, BUDGET_MAX_M_S = 1e-9, 1e6
 
 

@@ -21,7 +21,7 @@ from scp_recon.errors import InputError
 GM_SUN_KM3_S2 = 132_712_440_041.279
 """DE440: Park et al. 2021."""
 OBLIQUITY = np.deg2rad(84_381.448 / 3600.0)
-"""Of the ecliptic of J2000, IAU 1976: the plane of JPL's elements."""
+"""Obliquity of the ecliptic of J2000, IAU 1976: the plane of JPL's elements."""
 ECLIPTIC_NORTH = np.array([0.0, -np.sin(OBLIQUITY), np.cos(OBLIQUITY)])
 """Its pole, J2000."""
 AU_KM = 149_597_870.7

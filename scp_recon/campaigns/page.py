@@ -58,14 +58,14 @@ SYMBOLS = {FEASIBLE: "circle"} | dict(
     zip(ENDS[1:], ("x", "circle-open", "cross", "diamond"), strict=True)
 )
 CURVES_MAX = 60
-"""In one chart."""
+"""Most curves in one chart."""
 LIFTED = 1.012
-"""Of sites off the surface, so that it does not hide them."""
+"""Scale that lifts sites off the surface, so that it does not hide them."""
 POINTS_PX, HEIGHT_PX, VIEW_PX = 11, 430, 560
 ABOVE = {"orientation": "h", "x": 0, "y": 1.0, "yanchor": "bottom"}
 """Where the legend of sites is."""
 BAR_PX, LINE_PX = 38, 30
-"""Of Plotly's buttons at the top, which nothing may be below, and of a line of the legend."""
+"""Heights of Plotly's buttons at the top, which nothing may be below, and of a legend's line."""
 
 
 def has_extras() -> bool:

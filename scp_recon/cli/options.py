@@ -272,7 +272,7 @@ def _count(text: str) -> int:
 
 
 BYTES_MAX = 100_000
-"""Of a file of 36 numbers with whatever is said of them."""
+"""Most bytes of a file of 36 numbers with comments."""
 
 
 def read_delivery(

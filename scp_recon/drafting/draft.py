@@ -195,7 +195,7 @@ def _three(value: float) -> float:
 
 
 HALF_WIDTHS_H = (4.0, 1.0, 0.5, 0.25)
-"""Of the local solar time about the site's best hour, tried in turn; the first is 8 to 16 h."""
+"""Half-widths of local solar time about the site's best hour, tried in turn; the first: 8 to 16 h."""
 DARK_DEG = 80.0
 """Least incidence of a site that is not worth a visit."""
 WINDOW_MIN_S, WINDOW_MAX_S = 120.0, 7200.0

@@ -30,7 +30,7 @@ AZIMUTHS, PLACES, LOOKS = 16, 24, 25
 TURNS = (0.0, 0.25, 0.5, 0.75, 1.0)
 """Share of the body's rotation with which a pass moves along."""
 ENOUGH = 0.3
-"""Of the way from a limit to the middle of its range: what a pass should keep where one can."""
+"""Share of the way from a limit to the middle of its range that a pass should keep where it can."""
 SUN_LINE_COST = 2.0
 """A burn too near the Sun line counts as so many."""
 

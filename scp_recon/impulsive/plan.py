@@ -22,7 +22,7 @@ from scp_recon.planning.plan import StagedPlan, Unit
 from scp_recon.scp.status import Status
 
 QUANTILE = 0.99
-"""Of the flights' commanded delta-v."""
+"""Quantile of the flights' commanded delta-v."""
 UNITS: dict[Unit, str] = {"m": "length", "m/s": "speed", "sigma": "sigma"}
 """Units of margins: of length or speed in the user's flow, or standard deviations."""
 

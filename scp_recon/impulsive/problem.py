@@ -56,7 +56,7 @@ __all__ = [
 ]
 
 FACETS, CONE_FACETS = 24, 8
-"""Of the polytopes about balls and cones where risk is split evenly."""
+"""Facets of the polytopes about balls and about cones where risk is split evenly."""
 
 NO_ERRORS = ComponentwiseErrors(0.0)
 PAIRS = {"units": "a length and a time", "final_sigma": "of position and of velocity, or None"}

@@ -164,4 +164,4 @@ class OneThread(ContextDecorator):
 
 
 one_thread = OneThread()
-"""Of this process."""
+"""The limit of this process, as a decorator or context."""

@@ -24,7 +24,7 @@ SCHEMA = "scp_recon.jobs/1"
 SYNC_S = 1.0
 """Seconds of work that a power cut may cost; what the process alone loses is nothing."""
 OUT = option("out")
-"""Of the folder in messages."""
+"""Name of the folder in messages."""
 PACKAGES = ("scp_recon", "numpy", "scipy", "cvxpy", "clarabel")
 """Packages on whose versions the last bits of a result depend."""
 

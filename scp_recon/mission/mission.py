@@ -109,7 +109,7 @@ class Mission:
     pictured_m_s: Array | None = None
     """Burns of the path along which landmarks are pictured, shape (m, 3); None for a coast."""
     deviation: Deviation | None = None
-    """Of flights' parameters from the scenario's, which rotation and site have already."""
+    """Deviation of flights' parameters from the scenario's, which rotation and site have already."""
     nominal: Mission | None = None
     """The mission that this one deviates from."""
 

@@ -342,7 +342,7 @@ def solid_of(body: Body, needed_by: str = option("truth", "polyhedron")) -> Mesh
 
 
 HALVINGS = 3
-"""Of the octahedron that becomes an ellipsoid: 512 facets. Of Itokawa's, at 500 m, 3e-4 of the pull is
+"""Halvings of an octahedron for an ellipsoid: 512 facets. Of Itokawa's, at 500 m, 3e-4 of the pull is
 lost by that."""
 
 

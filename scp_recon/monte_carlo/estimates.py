@@ -28,8 +28,8 @@ TESTS_MAX = 2
 """Tests, the last of which certifies a plan or none."""
 
 TEST_CONFIDENCE = 0.975
-"""Of a test's interval. Each of its ends alone has 98.75 %: a plan whose probability is just what was
-required passes one test at most 1.25 times in 100, and one of two at most 2.5 times."""
+"""Confidence of a test's interval. Each of its ends alone has 98.75 %: a plan whose probability is just
+what was required passes one test at most 1.25 times in 100, and one of two at most 2.5 times."""
 
 TEST_SIZE = 2
 """Flights of a test over those of a round. The surplus of a plan comes mainly from the error of the

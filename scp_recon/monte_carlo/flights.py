@@ -40,7 +40,7 @@ SAMPLE_STEP_S = 60.0
 
 TIME_BIN_S, DISTANCE_BIN_M = 0.5, 0.1
 DV_BIN = 1e-5
-"""Of commanded delta-v, over the most that is expected."""
+"""Bin of commanded delta-v, over the most that is expected."""
 PLAIN = 10_000
 """Flights that are counted plainly before an interval's width asks for strata."""
 LIMITS = Limits(seconds=3600.0)
@@ -49,7 +49,7 @@ TERMINAL_KEPT = 5000
 """Final states kept for the normality test, whose distribution is tabulated up to this number."""
 TAIL = 0.5 * (1.0 - CONFIDENCE)
 BLOCKS = 20
-"""Of draws in a job."""
+"""Blocks of draws in a job."""
 DRAW, TIMES = 0.09, (1.1, 1.3, 1.6, 2.0, 3.0, 4.0)
 """Time of a draw by the law over that of a flight sampled at given times; and draws per plain flight
 that are tried."""
@@ -131,7 +131,7 @@ def run_block(config: Flyer, block: tuple[int, int]) -> FlightBlock:
 
 
 FIGURES = "closest_m", "executed_dv_m_s", "commanded_dv_m_s"
-"""Of each flight: smallest distance from the body's centre, total delta-v executed and commanded."""
+"""A flight's smallest distance from the body's centre, total delta-v executed and commanded."""
 
 
 @dataclass(eq=False)

@@ -179,7 +179,7 @@ CONTENDS = 0.3
 """Share of the largest probability of failing, from which on a node has a part in sorting."""
 
 LEVELS = COUNT // 2
-"""Of how near a draw comes: next to a limit, near, and surely not."""
+"""Classes of how near a draw comes: next to a limit, near, and surely not."""
 
 
 def surveyed(law: Law, flights: SampledFlights) -> tuple[Law, Survey]:

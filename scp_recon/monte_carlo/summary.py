@@ -23,12 +23,12 @@ from scp_recon.scenario.fields import ByName, Line, Section
 
 SCHEMA = "scp_recon.montecarlo/1"
 MARK = b'"schema": "scp_recon.montecarlo/'
-"""In every file of flights, of any version."""
+"""Text in every file of flights, of any version."""
 FILE_NAME, MISSES = "montecarlo.json", "montecarlo_miss_*.json"
-"""Of the flights of a plan, and of those that miss a burn."""
+"""Files of a plan's flights, and of those that miss a burn."""
 
 COMPONENTS = ("x", "y", "z", "vx", "vy", "vz")
-"""Of the final state, J2000."""
+"""Components of the final state, J2000."""
 WIDER = 1.25
 """Sampled over predicted sigma of the final state beyond which the linear law is said to miss it."""
 ONE_SIGMA, TWO_SIGMA, CLOSEST = 0.15866, 0.02275, 0.003

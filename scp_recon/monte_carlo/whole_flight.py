@@ -25,7 +25,7 @@ from scp_recon.physics.flow import interpolate
 SAMPLE_STEP_S = 30.0
 """Longest time between two samples of a flight."""
 PARTS = 30
-"""Of the time between two samples: a second each."""
+"""Parts of the time between two samples, a second each."""
 BENDS = 4.0
 """Times the dip h^2 |m''| / 8 of a parabola that a margin may dip between two samples h apart. With
 two, a margin that falls and rises at one speed would be missed where it turns between them."""

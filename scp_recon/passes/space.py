@@ -28,7 +28,7 @@ from scp_recon.scenario.body import Design
 from scp_recon.scenario.schema import Scenario, ScheduleRules
 
 BURNS_LEAST, BURNS_MAX = 3, 8
-"""Of a design, the least between given states."""
+"""Numbers of burns of a design; the least is of one between given states."""
 WINDOWS_MAX = 24
 """Lighting windows in the span of dates, at most; passes are planned about each."""
 WINDOW_AT = 0.43

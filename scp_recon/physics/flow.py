@@ -227,7 +227,7 @@ def _moment(forces: ForceModel, time: Array, shape: tuple[int, ...]) -> Moment |
 
 
 SHARES = (0.0, 0.5, 0.5, 1.0)
-"""Of a step's length, at its four stages."""
+"""Shares of a step's length at its four stages."""
 
 
 def runge_kutta(

@@ -158,7 +158,7 @@ class HarmonicField:
     def _solid_harmonics(
         self, x: Any, y: Any, z: Any, count: int
     ) -> tuple[dict[tuple[int, int], Any], list[tuple[Any, Any]]]:
-        """Of V_nm + i W_nm = H_nm (x + iy)^m (R / r^2)^m, for all n < count: H_nm, and what it turns.
+        """H_nm in V_nm + i W_nm = H_nm (x + iy)^m (R / r^2)^m for all n < count, and its factor.
 
         The recursions are those of Montenbruck & Gill, eqs. 3.29 to 3.31, of which all but the powers
         of x + iy is real.
@@ -327,7 +327,7 @@ class PolyhedronField:
         return np.asarray(self._density * (found[9:] - np.einsum("ijn,jn->in", dyads, at)))
 
     def _solid_angles(self, at: Array, squares: Array, distances: Array) -> Array:
-        """Of the facets, (m, n): van Oosterom & Strackee 1983, from distances and sides alone."""
+        """Solid angles of facets, (m, n), from distances and sides: van Oosterom & Strackee 1983."""
         a, b, c = distances[self.facets.T]
         aa, bb, cc = squares[self.facets.T]
         opposite_a, opposite_b, opposite_c = self._sides[..., None]

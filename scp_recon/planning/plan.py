@@ -64,7 +64,7 @@ class PlanningProblem(Protocol):
 
 
 Unit = Literal["m", "m/s", "sigma"]
-"""Of a margin in SI; sigma is a standard deviation on the normal quantile scale."""
+"""Units of a margin in SI; sigma is a standard deviation on the normal quantile scale."""
 
 NOT_CHECKED = "not checked"
 """What is said of a plan that was not verified yet."""

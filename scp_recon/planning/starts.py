@@ -31,7 +31,7 @@ KNOWN = 1e-4
 """Relative reduction of the merit at which a P3 stops that leads to P2: optima differ by more."""
 
 BEND, BURN = 0.5, 0.75
-"""Of a random flight's path and burns before it is made to fly, in the mission's units, 1 sigma."""
+"""1 sigma of a random flight's path and burns before it is made to fly, in the mission's units."""
 
 
 def plan_from_several(

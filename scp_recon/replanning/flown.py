@@ -33,10 +33,10 @@ from scp_recon.verification.reintegration import (
 )
 
 PATH_ERROR_M, COVARIANCE_ERROR = 1e-2, 1e-6
-"""Of a file's nodes: in metres with speeds over one unit of time, and relative in scaled units."""
+"""Tolerances of a file's nodes: in m, with speeds over one unit of time; relative in scaled units."""
 
 LOST_SIGMAS = 3.0
-"""Of the final dispersion that a plan predicts, which a flight of it leaves in less than 0.3 %."""
+"""Sigmas of the predicted final dispersion, which fewer than 0.3 % of a plan's flights exceed."""
 
 
 @dataclass(frozen=True, eq=False)

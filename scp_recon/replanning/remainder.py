@@ -36,7 +36,7 @@ from scp_recon.scenario.load import override
 from scp_recon.scenario.schema import Scenario
 
 UNITS_RATIO_MAX = 30.0
-"""Of distances or speeds: kilometres are a thousand metres, and no flight errs by the root of that."""
+"""Ratio of distances or speeds: kilometres are a thousand metres; no flight errs by the root of that."""
 UNLIKELY = 1e-4
 """Probability of a state as far from the prediction, below which it hardly is that of this flight."""
 SURE_SIGMAS = 5.0

@@ -39,7 +39,7 @@ from scp_recon.simulation.record import Record
 LEVELS = 3
 """Heights at which burns are named."""
 OUTLINES_SHOWN = 5
-"""Of the field of view, over the window."""
+"""Outlines of the field of view, over the window."""
 CONVERGENCE = (
     ("merit (mm/s)", ("merit",), 1e3),
     ("change of merit: predicted, and dotted actual (mm/s)", ("predicted", "actual"), 1e3),

@@ -24,7 +24,7 @@ Chart = dict[str, Any]
 """A key that is an identifier, title and note, and the data and layout of Plotly's figure."""
 
 PLANS = COLOURS
-"""Of overlaid plans, and of the curves in one chart."""
+"""Colours of overlaid plans, and of the curves in one chart."""
 DASHES = ("solid", "dash", "dot", "dashdot", "longdash", "longdashdot")
 """Line styles that tell curves apart in print without colour."""
 FLIGHTS = ("#8fa9bb", "#c9a791", "#8cb8a9", "#bfa9b6", "#c2b28d", "#9db9c6")

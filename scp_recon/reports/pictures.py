@@ -25,7 +25,7 @@ from scp_recon.planning.primer import PrimerHistory
 from scp_recon.scenario.schema import Scenario
 
 WIDTH_IN = 7.0
-"""Of a figure across the page."""
+"""Width of a figure across the page."""
 
 HOUR_S = 3600.0
 ROWS_MAX = 12
@@ -49,7 +49,7 @@ STYLE = {
     "savefig.dpi": 200,
     "svg.hashsalt": "scp_recon",
 }
-"""Of all pictures; C0 to C5 are blue, vermilion, green, purple, orange and sky blue."""
+"""Settings of all pictures; C0 to C5 are blue, vermilion, green, purple, orange and sky blue."""
 
 
 @contextmanager

@@ -318,7 +318,7 @@ def _read(path: Path, name: str, camera: Camera) -> Shown:
     passed_over, record = list[str](), None
 
     def flights(names: str) -> list[Summary]:
-        """Those of the plan, in files beside it."""
+        """Summaries of the plan's flights, in files beside it."""
         found = {file: read_summary(file) for file in sorted(folder.glob(names))}
         others = [file for file, one in found.items() if not one.is_of(solution)]
         passed_over.extend(f"{file}: flights of another plan" for file in others)

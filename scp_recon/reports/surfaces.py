@@ -25,11 +25,11 @@ TURNS = 36
 RING = 24
 """Points of a tube's cross section."""
 FACETS_MAX = 12_000
-"""Of a mesh as it is drawn: more would make the file heavy and the view slow."""
+"""Most facets of a drawn mesh: more would make the file heavy and the view slow."""
 HALVINGS = 4
 """Halvings of an octahedron's sides to draw an ellipsoid: 2,048 facets."""
 STEPS, BISECTIONS = 48, 30
-"""Of the search along a ray: even steps until the ray is below the surface, and bisections after."""
+"""Even steps along a ray until it is below the surface, and bisections after."""
 NEIGHBOURS = 3
 """Vertices between which the radius along a direction is averaged."""
 

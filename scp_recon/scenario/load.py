@@ -28,10 +28,10 @@ DOTS_MAX = 200
 """Beside those of numbers, in a line: what has more nests without end."""
 NUMBER = re.compile(r"(?<![\w.])[+-]?\d[\d_]*\.\d[\d_]*(?:[eE][+-]?\d+)?(?![\w.])")
 PARTS_MAX = 4
-"""Of a dotted entry: knowledge.body.companion.gm_m3_s2."""
+"""Most parts of a dotted entry: knowledge.body.companion.gm_m3_s2."""
 NO_FILE = os.strerror(errno.ENOENT).lower()
 BASES_MAX = 8
-"""Of files that are each the base of the one before."""
+"""Most files that are each the base of the one before."""
 
 
 def load_scenario(path: Path | str | None = None, overrides: Sequence[str] = ()) -> Scenario:

@@ -20,9 +20,9 @@ TT_MINUS_TAI_S = 32.184
 K_S, EB, M0, M1 = 1.657e-3, 1.671e-2, 6.239996, 1.99096871e-7
 """In s, 1, rad and rad/s."""
 NS = 1_000_000_000
-"""In a second."""
+"""Nanoseconds in a second."""
 YEAR_MAX = 9998
-"""Of a date that is converted: the calendar ends a year later."""
+"""Last year of a date that is converted: the calendar ends a year later."""
 
 FIRST_TAI_MINUS_UTC_S = 10
 LEAPS = (
