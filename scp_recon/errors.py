@@ -143,7 +143,7 @@ def only_with(needed: str, **given: object) -> None:
 
 
 EXACT = 2.0**53
-"""Above it a float such as 1e4 need not be the whole number that was meant."""
+"""Bound of whole numbers: a float above it need not be the one that was meant."""
 
 
 def whole_number(entry: str, given: object, low: int, high: int) -> int:

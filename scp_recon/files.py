@@ -18,9 +18,9 @@ from scp_recon.errors import InputError
 
 LOCK = ".lock"
 PICTURE = b"atplotlib"
-"""In pictures of the formats that name the program which wrote them."""
+"""Text in pictures of the formats that name the program which wrote them."""
 PAGE = b'<meta name="generator" content="scp_recon">'
-"""In every page."""
+"""Text in every page."""
 ENDS = 1_000_000
 """Bytes at either end of a file that are searched for a mark."""
 SILENT_S = 30.0

@@ -126,7 +126,7 @@ class Program:
 
 
 Transcription = Callable[[FlybyProblem, Arcs, Facets | None, Start, bool], Program]
-"""From (problem, arcs, facets of P2 or None for P3, start, whether violations will be weighed)."""
+"""Makes a program from problem, arcs, facets (None for P3), start, and whether violations are weighed."""
 
 
 @dataclass(frozen=True)

@@ -87,7 +87,7 @@ SecondOrderCone = tuple[Array, Array, Array]
 def _second_order_cone(
     origin: Array, matrix: Array, linear: Array, constant: Array | float
 ) -> SecondOrderCone:
-    """Cone || matrix (y - origin) || <= linear'(y - origin) + constant; a matrix (3, 3) is all nodes'."""
+    """Cone || matrix (y - origin) || <= linear'(y - origin) + constant; one matrix serves all nodes."""
     matrices = np.broadcast_to(matrix, (len(origin), 3, 3))
     both = np.concatenate([linear[:, None], matrices], axis=1)
     return both, origin, np.reshape(constant, (-1, 1)) * np.eye(1, 4)

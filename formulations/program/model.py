@@ -98,7 +98,7 @@ class StateModel:
 
 
 StateModelWriter = Callable[[cp.Variable, Numbers], StateModel]
-"""From all controls; what changes between iterations is among the numbers."""
+"""Writes the model of all controls; what changes between iterations is among the numbers."""
 
 
 @dataclass(frozen=True)

@@ -137,10 +137,10 @@ def request_of(found: Design, options: PlanOptions) -> PlanRequest:
 # --- lighting windows ----------------------------------------------------------------------------
 
 DAYS_MAX = 100.0
-"""At most; the span may begin as far from the epoch. The planets, which two-body motion
+"""Most days of a span, and of its begin from the epoch. The planets, which two-body motion
 leaves out, turn Bennu's direction of the Sun by 0.001 deg in 100 days, and by 0.02 deg in 400."""
 MARK = b"opens_tdb,closes_tdb,"
-"""At the head of every table of windows."""
+"""Head of every table of windows."""
 
 
 def tdb(scenario: Scenario, time_s: float) -> str:

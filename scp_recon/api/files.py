@@ -101,7 +101,7 @@ OLD = "old_"
 EXPORTS = "export"
 """Folder of the plan's exports there."""
 MARK = b'"schema": "scp_recon.solution/'
-"""In every file of a plan."""
+"""Text in every file of a plan."""
 
 
 @contextmanager

@@ -23,7 +23,7 @@ GM_SUN_KM3_S2 = 132_712_440_041.279
 OBLIQUITY = np.deg2rad(84_381.448 / 3600.0)
 """Obliquity of the ecliptic of J2000, IAU 1976: the plane of JPL's elements."""
 ECLIPTIC_NORTH = np.array([0.0, -np.sin(OBLIQUITY), np.cos(OBLIQUITY)])
-"""Its pole, J2000."""
+"""Pole of the ecliptic, J2000."""
 AU_KM = 149_597_870.7
 """IAU 2012 resolution B2."""
 DAY_S = 86_400.0

@@ -107,7 +107,7 @@ Real = Annotated[float, Field(ge=-1e15, le=1e15)]
 LATITUDE, LONGITUDE = "site.latitude_deg", "site.longitude_deg"
 NAME, EPOCH = "site.name", "epoch.tdb"
 STRIDE = np.sqrt(2.0)
-"""Its multiples order spread sites; those of the golden ratio are their longitudes."""
+"""Number whose multiples order spread sites; those of the golden ratio are their longitudes."""
 DAYS_MAX = 440.0
 """Longest search for windows, and farthest from the epoch: two-body motion is off by 0.02 deg there, at
 Bennu."""

@@ -444,4 +444,4 @@ COMMANDS = {
         *(report, explore, export, new, windows, scenarios, schema),
     )
 }
-"""By name, in the order of the help."""
+"""Commands by name, in the order of the help."""

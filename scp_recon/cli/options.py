@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from scp_recon.replanning.remainder import Delivery
 
 WHOLE = re.compile(r"[+-]?[0-9]{1,20}")
-"""Longer ones are beyond every bound, and slow to read."""
+"""Whole number of at most 20 digits: longer ones are beyond every bound, and slow to read."""
 
 
 def whole(text: str) -> int | str:

@@ -107,7 +107,7 @@ TEMPLATES = files("scp_recon") / "data" / "drafts"
 SIGMA_SHARE = 0.01
 """Assumed 1 sigma of the initial state, all three axes together, over distance and speed."""
 DISTANCES, SAFETY = (1.7, 2.6), 1.5
-"""In reference radii, about what Reconnaissance B keeps: to the site, and from the centre."""
+"""Distances in reference radii, to the site and from the centre; Reconnaissance B keeps about these."""
 
 
 def draft_text(draft: Draft) -> str:

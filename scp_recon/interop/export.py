@@ -188,7 +188,7 @@ def _check(coasts: Sequence[Coast], mission: Mission, solution: Solution, until_
 SPACECRAFT_ID = -999
 """Default number of the spacecraft; NAIF's are negative, and this one is not assigned."""
 UNNAMED_BODY_ID = 9_999_999
-"""For a body whose scenario has no `body.naif_id`."""
+"""Number of a body whose scenario has no `body.naif_id`."""
 LINE = 100
 
 

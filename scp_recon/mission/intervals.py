@@ -136,7 +136,7 @@ def size(given: Any) -> float | None:
 # --- quantities -------------------------------------------------------------------------------------
 
 J2_ENDS = 0.0, 0.5
-"""At the reference radius; Itokawa, twice as long as thick, has half of the latter."""
+"""Ends of J2 at the reference radius; Itokawa, twice as long as thick, has half of the larger."""
 
 
 J2_SLACK = 0.01

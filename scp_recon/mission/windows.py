@@ -68,7 +68,7 @@ class Lighting:
 
 SCAN_STEP_S = 20.0
 SCANS_PER_ROTATION = 500
-"""At least: where lighting turns by less than a degree from one look to the next."""
+"""Fewest scans of a rotation: lighting turns by less than a degree from one look to the next."""
 SCANS_MAX = 2_000_000
 """Four hundred and sixty days of a body that turns in more than 2.8 hours."""
 SCANS_AT_ONCE = 50_000

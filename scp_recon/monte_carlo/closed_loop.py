@@ -29,7 +29,7 @@ MEASURED = 6
 """Standard normal numbers that a measurement draws."""
 
 LEAST_LEAD_S = 1.0
-"""From a measurement to the burn that is planned from it, where navigation has no lead at all."""
+"""Time from a measurement to the burn planned from it, where navigation has no lead at all."""
 
 
 def due(policy: Sequence[CutOff], after_s: float, until_s: float) -> Iterator[float]:
@@ -123,7 +123,7 @@ class Replan(CutOff):
 
 
 Replans = tuple[Replan, ...]
-"""In the order of their cut-offs and burns."""
+"""Plans of the rest of flights, in the order of their cut-offs and burns."""
 
 
 def cut_offs_s(scenario: Scenario) -> dict[int, float]:

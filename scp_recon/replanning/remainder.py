@@ -36,13 +36,13 @@ from scp_recon.scenario.load import override
 from scp_recon.scenario.schema import Scenario
 
 UNITS_RATIO_MAX = 30.0
-"""Ratio of distances or speeds: kilometres are a thousand metres; no flight errs by the root of that."""
+"""Ratio of distances or speeds: kilometres are 1000 metres; no flight errs by the root of that."""
 UNLIKELY = 1e-4
 """Probability of a state as far from the prediction, below which it hardly is that of this flight."""
 SURE_SIGMAS = 5.0
 """Multiple of a burn's errors beyond which a measurement is unlikely to be of the planned burn."""
 LEAST_SPREAD = 1e-6
-"""In units of length and speed, added to every spread: a millimetre is no contradiction."""
+"""Spread in units of length and speed that is added to each: a millimetre is no contradiction."""
 
 FRAMES = ("j2000", "sun_north")
 MEASURED = option("measured_burns")

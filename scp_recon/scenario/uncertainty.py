@@ -29,7 +29,7 @@ MATRIX_TOLERANCE = 1e-6
 """Tolerance of a covariance over the product of its two sigmas: rounding of printed digits."""
 
 LEAST_EIGENVALUE = 1e-10
-"""Least eigenvalue of a measurement's correlations: below it, weights by the inverse are lost in rounding."""
+"""Least eigenvalue of a measurement's correlations: below, weights by the inverse lose all digits."""
 
 LEAST_SIGMA, LARGEST_SIGMA = 1e-12, 1e12
 """In m or m/s, of a sigma that is not zero: squares of others are lost in rounding, or overflow."""
