@@ -31,6 +31,7 @@ from scp_recon.simulation.basilisk.plant import STEP_S, Plant, module
 from scp_recon.simulation.estimator import AttitudeFilter, SensorSigmas
 from scp_recon.simulation.flight import Actuators
 from scp_recon.simulation.guidance import CONTROL_PERIOD_S, Firing, FlightPlan
+from scp_recon.simulation.vehicle import Vehicle
 
 BANDWIDTH_RAD_S = 0.02
 """Natural frequency about the axis of largest inertia, critically damped: a flip settles in 15 min."""
@@ -65,31 +66,7 @@ def build_flight_software(
     known = messaging.VehicleConfigMsgPayload(ISCPntB_B=inertia, massSC=vehicle.mass.mass_kg)
     config = messaging.VehicleConfigMsg().write(known)
     navigator = Navigator(plan, commands, sensors, attitude_filter, times_s)
-    tracking = module(
-        attTrackingError.attTrackingError(),
-        {"attNavInMsg": navigator.navigation, "attRefInMsg": navigator.reference},
-    )
-    # Gains for J (theta'' + 2 w theta' + w^2 theta) = 0, with MRPs of a quarter of the angle.
-    steering = module(
-        mrpSteering.mrpSteering(),
-        {"guidInMsg": tracking.attGuidOutMsg},
-        K1=2.0 * BANDWIDTH_RAD_S,
-        K3=0.0,
-        omega_max=SLEW_RATE_RAD_S,
-        ignoreOuterLoopFeedforward=True,
-    )
-    servo = module(
-        rateServoFullNonlinear.rateServoFullNonlinear(),
-        {
-            "guidInMsg": tracking.attGuidOutMsg,
-            "rateSteeringInMsg": steering.rateCmdOutMsg,
-            "vehConfigInMsg": config,
-            "rwParamsInMsg": plant.wheel_config,
-            "rwSpeedsInMsg": wheels.rwSpeedOutMsg,
-        },
-        P=2.0 * BANDWIDTH_RAD_S * max(vehicle.mass.inertia_kg_m2),
-        Ki=-1.0,
-    )
+    tracking, steering, servo = _pointing(vehicle, plant, navigator, config)
     management = module(
         thrMomentumManagement.thrMomentumManagement(),
         {"rwSpeedsInMsg": wheels.rwSpeedOutMsg, "rwConfigDataInMsg": plant.wheel_config},
@@ -141,6 +118,38 @@ def build_flight_software(
              management, impulses, dumping, firer]
     # fmt: on
     return order, navigator, allocator, firer
+
+
+def _pointing(
+    vehicle: Vehicle, plant: Plant, navigator: Navigator, config: messaging.VehicleConfigMsg
+) -> tuple[sysModel.SysModel, sysModel.SysModel, sysModel.SysModel]:
+    """Build the modules from the attitude's error to the torque: tracking, steering and servo."""
+    tracking = module(
+        attTrackingError.attTrackingError(),
+        {"attNavInMsg": navigator.navigation, "attRefInMsg": navigator.reference},
+    )
+    # Gains for J (theta'' + 2 w theta' + w^2 theta) = 0, with MRPs of a quarter of the angle.
+    steering = module(
+        mrpSteering.mrpSteering(),
+        {"guidInMsg": tracking.attGuidOutMsg},
+        K1=2.0 * BANDWIDTH_RAD_S,
+        K3=0.0,
+        omega_max=SLEW_RATE_RAD_S,
+        ignoreOuterLoopFeedforward=True,
+    )
+    servo = module(
+        rateServoFullNonlinear.rateServoFullNonlinear(),
+        {
+            "guidInMsg": tracking.attGuidOutMsg,
+            "rateSteeringInMsg": steering.rateCmdOutMsg,
+            "vehConfigInMsg": config,
+            "rwParamsInMsg": plant.wheel_config,
+            "rwSpeedsInMsg": plant.wheels.rwSpeedOutMsg,
+        },
+        P=2.0 * BANDWIDTH_RAD_S * max(vehicle.mass.inertia_kg_m2),
+        Ki=-1.0,
+    )
+    return tracking, steering, servo
 
 
 class Allocator(sysModel.SysModel):
