@@ -126,7 +126,7 @@ class Program:
 
 
 Transcription = Callable[[FlybyProblem, Arcs, Facets | None, Start, bool], Program]
-"""Makes a program from problem, arcs, facets (None for P3), start, and whether violations are weighed."""
+"""Makes a program of problem, arcs, facets (None for P3), start, and whether violations are weighed."""
 
 
 @dataclass(frozen=True)

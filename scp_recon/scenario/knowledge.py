@@ -40,7 +40,7 @@ class KnownBody(Sparse):
     prime_meridian_rate_deg_day: NonNegative | None = None
     """1 sigma in deg/day of the spin rate, about the phase at the epoch."""
     companion: KnownCompanion | None = None
-    """Of the companion."""
+    """1 sigma of the companion's parameters."""
 
 
 class KnownSpacecraft(Sparse):
@@ -73,11 +73,11 @@ class Knowledge(Sparse):
     """
 
     body: KnownBody | None = None
-    """Of the body."""
+    """1 sigma of the body's parameters."""
     spacecraft: KnownSpacecraft | None = None
-    """Of the spacecraft."""
+    """1 sigma of the spacecraft's parameters."""
     site: KnownSite | None = None
-    """Of the site."""
+    """1 sigma of the site's position and normal."""
     names: Annotated[tuple[Line, ...], Field(min_length=2, max_length=20)] | None = None
     """Entries of the scenario that have a covariance, such as body.gm_m3_s2; vectors count three."""
     covariance: tuple[tuple[Component, ...], ...] | None = None

@@ -373,7 +373,7 @@ class Policy(Section):
     """With "open" all burns are fixed before departure. With "feedback" each that has a cut-off in the
     flight is its nominal value and gains times the deviation estimated there."""
     cost: Cost = "dv99"
-    """Of the burns' sizes summed, with feedback: that of the plan itself, the mean, or the 99 %
+    """Sum of the burns' sizes that a plan with feedback makes least: its own, the mean, or the 99 %
     quantile."""
 
 
